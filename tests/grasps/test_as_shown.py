@@ -14,7 +14,6 @@ from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_gras
 
 from fungrasp.evaluation import evaluate
 from fungrasp.evaluation.grasp_quality import static_quality
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet, save_human_grasps, save_robot_grasps
 from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge, place_marks, with_shown_places
 from fungrasp.hands.correspondence import correspond
@@ -32,7 +31,7 @@ MOVED = {
 def judged(grasps: RobotGraspSet, touching: bool | None = None) -> AsShown:
     contacts = ShownContacts.of(grasps)
     assert contacts is not None
-    palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    palm = grasps.wrist_pose_object
     flags = None if touching is None else np.full(contacts.wanted.shape, touching)
     return ShownJudge(allegro_hand(), grasped_objects())(palm, grasps.joint_positions, contacts, flags)
 

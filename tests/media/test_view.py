@@ -9,7 +9,6 @@ import pytest
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import load_robot_grasps, save_robot_grasps
 from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
 from fungrasp.media.grasp_pages import in_the_hold
@@ -72,7 +71,7 @@ def test_the_hand_is_drawn_as_it_held(robot, objects):
     judge = ShownJudge(robot.load_hand(), objects)
     shown = ShownContacts.of(held)
     assert shown is not None
-    palm = compose(invert(held.object_pose), held.wrist_pose)
+    palm = held.wrist_pose_object
     found = judge(palm, held.joint_positions, shown, result.hold.touching[:, 1:])
     np.testing.assert_allclose(1e3 * found.place_error[row], result.outcomes.place_error_mm[row], atol=1e-6)
     assert np.abs(held.joint_positions - robot.joint_positions)[row].max() > 1e-3

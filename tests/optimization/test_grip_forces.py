@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from planned_grasps import belief, grasps_and_objects, hand
 
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.friction_cones import outside_cones
 from fungrasp.optimization.grip_forces import (
@@ -94,7 +93,7 @@ def test_torques_of_grasps_grow_with_the_load_to_their_limits():
     grasps, objects = grasps_and_objects()
     names, b = grasps.object_name.tolist(), belief()
     around = CollisionScene.settled(names, b.object_pose, objects)
-    palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    palm = grasps.wrist_pose_object
     joints = hand().independent(grasps.joint_positions)
     models = [objects[name] for name in names]
     servos = hand().actuators.values()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
-from fungrasp.geometry.poses import compose, invert
+from fungrasp.geometry.poses import compose
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.hand_state import HandPoints, HandState
@@ -247,7 +247,7 @@ def test_what_is_lowered_onto_its_table_has_it_at_zero():
 def test_without_adaptation_grasps_move_with_the_object_unchanged():
     grasps, _ = grasps_and_objects()
     p = planned(belief(), settings=MotionSettings(adapt=None))
-    in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
+    in_object = grasps.wrist_pose_object
     np.testing.assert_allclose(p.grasp_palm_pose, in_object, atol=1e-12)
     np.testing.assert_allclose(p.grasp_joints, hand().independent(grasps.joint_positions), atol=1e-12)
     assert np.abs(plan().grasp_joints - p.grasp_joints).max() > 1e-4

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import UnknownNameError
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects
 from fungrasp.grasps.grasp_files import load_human_grasps
 from fungrasp.hands import load_hand
@@ -55,7 +54,7 @@ def assert_same(a: RobotGraspSet, b: RobotGraspSet, atol: float) -> None:
 
 
 def _in_object(grasps: RobotGraspSet) -> np.ndarray:
-    return compose(invert(grasps.object_pose), grasps.wrist_pose)
+    return grasps.wrist_pose_object
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -7,7 +7,7 @@ import pytest
 from planned_grasps import grasps_and_objects, scene, start
 from task_scenes import hand, plain, ready, run, stay
 
-from fungrasp.geometry.poses import compose, invert
+from fungrasp.geometry.poses import compose
 from fungrasp.simulation import MujocoCpuEngine, SceneSettings, build_scene
 from fungrasp.task import Action, LiftProtocol, LiftTask
 
@@ -38,7 +38,7 @@ def test_fingers_start_half_closed():
     limits = hand().joint_limits
     expected = np.clip(0.5 * grasps.joint_positions, limits[:, 0], limits[:, 1])
     np.testing.assert_allclose(task.engine.joint_positions, expected, atol=0.02)
-    wanted = compose(task.settled_pose, compose(invert(grasps.object_pose), grasps.wrist_pose))
+    wanted = compose(task.settled_pose, grasps.wrist_pose_object)
     np.testing.assert_allclose(task.engine.wrist_frame, wanted, atol=1e-12)
 
 

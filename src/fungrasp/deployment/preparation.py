@@ -12,7 +12,6 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
-    invert,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     relative,
@@ -221,7 +220,7 @@ class GraspPreparer(Preparer):
         """Return why the arm can't follow a rough motion, straight to the grasp, then up, as a phrase; "" if
         it can. object_pose: as for ``prepare``; arm: its initial joints [rad], shape [A]."""
         start, fingers = self._start(grasp, object_pose)
-        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
+        target = compose(object_pose[None], grasp.wrist_pose_object)[0]
         share = np.linspace(0.0, 1.0, 9)[:, None]
         # A start that was turned upwards turns back on the way.
         angle = np.linalg.norm(rotation_vector(relative(start, target)[3:]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
+from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, project_to_surface
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.as_shown import ShownContacts, ShownJudge, shown_places
@@ -174,7 +174,7 @@ def _quality(
     exact: bool,
 ) -> StaticQuality:
     kinematics = HandKinematics(hand, len(robot))
-    wrist = compose(invert(robot.object_pose), robot.wrist_pose)
+    wrist = robot.wrist_pose_object
     kinematics.update(wrist, hand.independent(robot.joint_positions))
     keypoints = kinematics.points(kinematics.body_points(hand.keypoint_names))
     names = sorted(set(robot.object_name.tolist()))
@@ -196,9 +196,8 @@ def _quality(
     centers, clearance, heights = _clearances(kinematics, spheres, bank, grid, robot)
     if exact:
         clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
-    nearest = [_nearest(clearance, spheres.link == link) for link in range(len(hand.links))]
-    by_link = np.stack([distance for _, distance in nearest], axis=1)
-    contacts = np.stack([centers[np.arange(len(robot)), sphere] for sphere, _ in nearest], axis=1)
+    nearest, by_link = spheres.nearest(clearance, len(hand.links))
+    contacts = np.take_along_axis(centers, nearest[..., None], axis=1)
     theirs = ShownContacts(robot.object_name, wanted, places, normals)
     shown = ShownJudge(hand, objects)(wrist, robot.joint_positions, theirs)
     residual, epsilon = _force_closure(contacts, by_link, bank, grid, models, exact)
@@ -246,14 +245,6 @@ def _clearances(
         clearance.append(bank.query(grid, centers[-1])[0] - spheres.radius[part])
         heights.append(transform_points(robot.object_rest_pose, centers[-1])[..., 2] - spheres.radius[part])
     return np.concatenate(centers, axis=1), np.concatenate(clearance, axis=1), np.concatenate(heights, axis=1)
-
-
-def _nearest(clearance: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return index and clearance of the nearest sphere in a mask, shape [N] each; infinite if the mask is
-    empty."""
-    masked = np.where(which, clearance, np.inf)
-    sphere = masked.argmin(axis=1)
-    return sphere, masked[np.arange(len(sphere)), sphere]
 
 
 def _force_closure(

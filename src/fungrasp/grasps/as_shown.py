@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, project_to_surface
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
@@ -172,20 +172,15 @@ def nearest_points(
     """
     centers = kinematics.points(spheres.points)
     clearance = bank.query(index, centers)[0] - spheres.radius
-    # Without the palm, link 0.
-    nearest = np.stack(
-        [
-            np.where(spheres.link == link, clearance, np.inf).argmin(axis=1)
-            for link in range(1, len(kinematics.hand.links))
-        ],
-        axis=1,
-    )
+    nearest, gap = (each[:, 1:] for each in spheres.nearest(clearance, len(kinematics.hand.links)))
     found = np.take_along_axis(centers, nearest[..., None], axis=1)
     points, outward = project_to_surface(bank, index, found)
-    return NearestPoints(found, np.take_along_axis(clearance, nearest, axis=1), points, outward)
+    return NearestPoints(found, gap, points, outward)
 
 
-def enough(shown: np.ndarray, wanted: np.ndarray, is_thumb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def holds_as_shown(
+    shown: np.ndarray, wanted: np.ndarray, is_thumb: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return whether N grasps are as shown, shape [N] bool, and the share of their wanted links that are,
     shape [N], NaN without wanted links.
 
@@ -232,7 +227,7 @@ class ShownJudge:
         error = np.linalg.norm(points - places, axis=-1)
         turned = (normals * near.outward).sum(axis=-1) < 0.0
         agree = wanted & touching & (error <= NEAR) & ~turned
-        holds, share = enough(agree, wanted, self._thumb)
+        holds, share = holds_as_shown(agree, wanted, self._thumb)
         by_thumb = wanted & self._thumb
         thumb = ~by_thumb.any(axis=1) | (agree & self._thumb).any(axis=1)
         lost = np.select([~touching, error > NEAR, turned], [0, 1, 2], 3)
@@ -295,9 +290,10 @@ def place_marks(
     shown = ShownContacts.of(grasp)
     if shown is None:
         return None
-    palm = compose(invert(grasp.object_pose), grasp.wrist_pose)
     judge = ShownJudge(hand or robot.load_hand(), objects)
-    found = judge(palm, grasp.joint_positions, shown, None if touching is None else touching[None])
+    found = judge(
+        grasp.wrist_pose_object, grasp.joint_positions, shown, None if touching is None else touching[None]
+    )
     wanted = shown.wanted[0]
     return PlaceMarks(shown.places[0, wanted], found.points[0, wanted], found.shown[0, wanted])
 

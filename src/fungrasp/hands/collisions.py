@@ -28,6 +28,18 @@ class CollisionSpheres(NamedTuple):
     geom: np.ndarray
     """Geom id in the bare hand's model, shape [P]."""
 
+    def nearest(self, clearance: np.ndarray, links: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return index and clearance [m] of each link's nearest sphere, shape [N, L] each; infinite clearance
+        for a link without spheres.
+
+        Args:
+            clearance: distances of the spheres from an object [m], shape [N, P].
+            links: number of links L.
+        """
+        of_links = [np.where(self.link == link, clearance, np.inf) for link in range(links)]
+        sphere, least = ([f(each, axis=1) for each in of_links] for f in (np.argmin, np.min))
+        return np.stack(sphere, axis=1), np.stack(least, axis=1)
+
 
 @lru_cache(maxsize=64)
 def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:

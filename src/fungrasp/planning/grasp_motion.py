@@ -146,8 +146,7 @@ class MotionPlanner:
         names = grasps.object_name.tolist()
         # From here on, the table is at zero, and plans are in the object frame.
         b = lowered(belief, table_below(names, belief.object_pose, belief.table_height, objects))
-        in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
-        palm, joints = in_object, hand.independent(grasps.joint_positions)
+        palm, joints = grasps.wrist_pose_object, hand.independent(grasps.joint_positions)
         if s.adapt is not None:
             palm, joints = adapt_to_settled_object(
                 hand, grasps, objects, b.object_pose, palm, joints, s.adapt

@@ -14,7 +14,7 @@ from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     rotate,
 )
-from fungrasp.grasps.as_shown import NEAR, TOUCH, enough, nearest_points
+from fungrasp.grasps.as_shown import NEAR, TOUCH, holds_as_shown, nearest_points
 from fungrasp.hands import Hand
 from fungrasp.hands.collisions import collision_spheres, self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics, partly_closed
@@ -146,7 +146,8 @@ def _cost(
     near = nearest_points(points.kinematics, collision_spheres(hand), problem.bank, problem.grid)
     off = np.linalg.norm(near.points - problem.surface, axis=-1)
     same_side, touching = (near.outward * problem.normals).sum(axis=-1) >= 0, near.clearance < TOUCH
-    holds, share = enough(wanted & touching & same_side & (off <= SAME_PLACE), wanted, points.match.is_thumb)
+    shown = wanted & touching & same_side & (off <= SAME_PLACE)
+    holds, share = holds_as_shown(shown, wanted, points.match.is_thumb)
     off = (wanted * np.where(touching, np.minimum(off, 2 * NEAR), 2 * NEAR)).sum(axis=1)
     cost = PLACE_COST * off / np.maximum(wanted.sum(axis=1), 1) + SHARE_COST * (1 - np.nan_to_num(share))
     cost += ELSEWHERE * ~holds

@@ -8,7 +8,6 @@ import numpy as np
 
 from fungrasp.geometry.poses import (
     compose,
-    invert,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     rotate,
@@ -88,7 +87,7 @@ class StartPoses:
         Returns:
             palm poses at the start and in the grasp, world frame, shape [W, 7] each.
         """
-        target = compose(object_pose, compose(invert(grasps.object_pose), grasps.wrist_pose))
+        target = compose(object_pose, grasps.wrist_pose_object)
         shift = rotate(target[:, 3:], np.tile(self._offset, (len(target), 1)))
         near = target.copy()
         near[:, :3] += shift

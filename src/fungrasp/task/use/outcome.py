@@ -114,11 +114,8 @@ def touched_parts(
     for model in different.values():
         rows = np.flatnonzero([other is model for other in models])
         bank, first = SignedDistanceBank([model.signed_distance]), np.zeros(len(rows), dtype=int)
-        for link in range(len(hand.links)):
-            members = np.flatnonzero(spheres.link == link)
-            if not len(members):
-                continue
-            gap = bank.query(first, centers[rows][:, members])[0] - spheres.radius[members]
-            nearest = members[gap.argmin(axis=1)]
-            touched[rows, link] = nearest_parts(model, centers[rows, nearest])
+        gap = bank.query(first, centers[rows])[0] - spheres.radius
+        nearest, least = spheres.nearest(gap, len(hand.links))
+        found = np.take_along_axis(centers[rows], nearest[..., None], axis=1).reshape(-1, 3)
+        touched[rows] = np.where(np.isfinite(least), nearest_parts(model, found).reshape(least.shape), "")
     return touched.astype(str)
