@@ -37,8 +37,9 @@ class CollisionSpheres(NamedTuple):
             links: number of links L.
         """
         of_links = [np.where(self.link == link, clearance, np.inf) for link in range(links)]
-        sphere, least = ([f(each, axis=1) for each in of_links] for f in (np.argmin, np.min))
-        return np.stack(sphere, axis=1), np.stack(least, axis=1)
+        sphere = np.stack([each.argmin(axis=1) for each in of_links], axis=1)
+        covered = np.isin(np.arange(links), self.link)
+        return sphere, np.where(covered, np.take_along_axis(clearance, sphere, axis=1), np.inf)
 
 
 @lru_cache(maxsize=64)
