@@ -47,14 +47,10 @@ def quality(name: str, method: str = "contact") -> StaticQuality:
 def assert_same(a: RobotGraspSet, b: RobotGraspSet, atol: float) -> None:
     """The same grasps relative to the object, whatever the world."""
     np.testing.assert_allclose(a.joint_positions, b.joint_positions, atol=atol)
-    for one, other in zip(_in_object(a), _in_object(b), strict=True):
+    for one, other in zip(a.wrist_pose_object, b.wrist_pose_object, strict=True):
         np.testing.assert_allclose(one[:3], other[:3], atol=atol)
         np.testing.assert_allclose(abs(one[3:] @ other[3:]), 1.0, atol=atol)
     np.testing.assert_array_equal(a.link_contacts, b.link_contacts)
-
-
-def _in_object(grasps: RobotGraspSet) -> np.ndarray:
-    return grasps.wrist_pose_object
 
 
 @pytest.mark.parametrize("method", METHODS)
