@@ -180,9 +180,9 @@ def nearest_points(
 
 def holds_as_shown(
     shown: np.ndarray, wanted: np.ndarray, is_thumb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return whether N grasps are as shown, shape [N] bool, and the share of their wanted links that are,
-    shape [N], NaN without wanted links.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return whether N grasps are as shown, shape [N] bool, whether a thumb link is as shown or none is
+    wanted, shape [N] bool, and the share of the wanted links that are as shown, shape [N], NaN without any.
 
     Args:
         shown, wanted: links that are as shown, and that should be, shape [N, S] bool.
@@ -190,7 +190,7 @@ def holds_as_shown(
     """
     share = shown.sum(axis=1) / np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
     thumb = ~(wanted & is_thumb).any(axis=1) | (shown & is_thumb).any(axis=1)
-    return thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9), share
+    return thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9), thumb, share
 
 
 class ShownJudge:
@@ -227,16 +227,14 @@ class ShownJudge:
         error = np.linalg.norm(points - places, axis=-1)
         turned = (normals * near.outward).sum(axis=-1) < 0.0
         agree = wanted & touching & (error <= NEAR) & ~turned
-        holds, share = holds_as_shown(agree, wanted, self._thumb)
-        by_thumb = wanted & self._thumb
-        thumb = ~by_thumb.any(axis=1) | (agree & self._thumb).any(axis=1)
+        holds, thumb, share = holds_as_shown(agree, wanted, self._thumb)
         lost = np.select([~touching, error > NEAR, turned], [0, 1, 2], 3)
         number = np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
         apart = np.linalg.norm(points[:, :, None] - places[:, None], axis=-1)
         apart = np.where(wanted[:, None, :], apart, np.inf).min(axis=-1)
         reason = np.select(
             [holds, ~wanted.any(axis=1), ~thumb],
-            ["", "no link is wanted", _most("the thumb", lost, by_thumb)],
+            ["", "no link is wanted", _most("the thumb", lost, wanted & self._thumb)],
             _most("fingers", lost, wanted & ~self._thumb),
         )
         return AsShown(

@@ -147,7 +147,7 @@ def _cost(
     off = np.linalg.norm(near.points - problem.surface, axis=-1)
     same_side, touching = (near.outward * problem.normals).sum(axis=-1) >= 0, near.clearance < TOUCH
     shown = wanted & touching & same_side & (off <= SAME_PLACE)
-    holds, share = holds_as_shown(shown, wanted, points.match.is_thumb)
+    holds, _, share = holds_as_shown(shown, wanted, points.match.is_thumb)
     off = (wanted * np.where(touching, np.minimum(off, 2 * NEAR), 2 * NEAR)).sum(axis=1)
     cost = PLACE_COST * off / np.maximum(wanted.sum(axis=1), 1) + SHARE_COST * (1 - np.nan_to_num(share))
     cost += ELSEWHERE * ~holds
