@@ -13,7 +13,7 @@ from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.grasps.as_shown import shown_places
 from fungrasp.hands.correspondence import correspond
 from fungrasp.objects.object_model import nearest_parts
-from fungrasp.planning import MotionPlanner, MotionSettings
+from fungrasp.planning import MotionPlanner
 from fungrasp.task import DIVERGED
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
@@ -52,7 +52,7 @@ def test_evaluate_adds_the_use_test():
     whole = result_json(result)
     assert whole["use"]["count"] == tested.sum()
     assert {trial["use_motion"] for trial in whole["trials"]} == set(result.use.motion.tolist())
-    planner = MotionPlanner(allegro_hand(), objects, MotionSettings(for_use=True))
+    planner = MotionPlanner(allegro_hand(), objects)
     plain = evaluate(good_grasps(), objects, plans=planner, threads=1)
     assert plain.use is None and "use" not in result_json(plain)
     np.testing.assert_array_equal(plain.outcomes.lifted_height_m, result.outcomes.lifted_height_m)

@@ -18,6 +18,7 @@ from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.wrench_resistance import (
     NO_GRIP,
     Grip,
+    lift_loads,
     torque_limits,
     unresisted_load,
     unresisted_share,
@@ -69,6 +70,14 @@ def test_a_pinch_beside_the_center_lets_the_object_turn():
 def test_weak_servos_leave_what_they_cannot_take(limit: float, left: float):
     """Each finger lifts ``limit`` over 0.1 m, of the 3 N of the worst load."""
     assert pinch(limit=limit)[0] == pytest.approx(left, abs=0.25)
+
+
+def test_lifting_takes_the_weight_and_a_disturbance_each_way():
+    loads = lift_loads(UP, np.array([2.0]), 0.5)[0]
+    assert loads.shape == (6, 6) and np.all(loads[:, 3:] == 0.0)
+    np.testing.assert_allclose(np.sort(loads[:, 2]), [-3, -2, -2, -2, -2, -1], atol=1e-12)
+    np.testing.assert_allclose(loads[:, :2].sum(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(loads[:, :2], axis=1).max(), 1.0)
 
 
 def test_slippery_objects_are_held_less():

@@ -185,20 +185,6 @@ def test_a_soft_hand_squeezes_farther_and_a_light_object_is_squeezed_softer():
     assert (np.abs(light).sum(axis=1) < 0.9 * np.abs(nominal).sum(axis=1)).all()
 
 
-def test_what_is_to_be_used_is_squeezed_for_its_load():
-    """By a pull of ten newtons for what is handed over, and by the weight as it turns for what is tilted."""
-    grasps, objects = grasps_and_objects()
-    tasks = ("rest", "drink", "hand over")
-    settings = MotionSettings(for_use=True)
-    asked = []
-    for task in tasks:
-        told = replace(grasps, task=np.full(len(grasps), task))
-        plans = MotionPlanner(hand(), objects, settings).plan(told, belief())
-        asked.append(np.abs(squeeze(plans)).sum())
-    plain = np.abs(squeeze(MotionPlanner(hand(), objects).plan(grasps, belief()))).sum()
-    assert asked[0] == plain and plain < asked[1] < asked[2]
-
-
 def test_grasps_may_have_settings_of_their_own():
     grasps, objects = grasps_and_objects()
     extra = {"force_scale": np.array([0.5, 1.0]), "press_in": np.array([0.0, S.press_in])}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -115,8 +115,7 @@ class LiftTest:
         if self.given_planner is not None and not isinstance(self.given_planner, GivenPlans):
             return self.given_planner
         spec = self.spec
-        motions = MotionSettings(for_use=spec.use)
-        motions = motions if spec.adapt else replace(motions, adapt=None)
+        motions = MotionSettings() if spec.adapt else MotionSettings(adapt=None)
         if self.given_policy is not None:
             return MotionPlanner(self.hand, self.objects, motions, spec.lift)
         selection = spec.selection_settings

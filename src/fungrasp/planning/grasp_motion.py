@@ -20,11 +20,9 @@ from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import CollisionScene
 from fungrasp.optimization.wrench_resistance import grip_of, lift_loads
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
-from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.setpoints import SETPOINT_PERIOD, WristSetpoint
-from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 
 TABLE_TOLERANCE = 0.005
 """Distance of a resting object from the nominal table [m] beyond which the table height is set to the
@@ -43,8 +41,6 @@ class MotionSettings(CheckedRecord):
     """Largest force by this rule [N]; heavy objects are squeezed as hard as their loads require."""
     disturbance: float = 0.5
     """Load that the squeeze should withstand in addition to the weight, in units of the weight."""
-    for_use: bool = False
-    """Whether the squeeze should also withstand the use motion of the task (``fungrasp.task.use``)."""
     squeeze_limit: float = 0.6
     """Largest offset of a joint's servo target from the grasp [rad]."""
     close_time: float = 0.6
@@ -247,14 +243,6 @@ def _setting(grasps: RobotGraspSet, name: str, default: float) -> np.ndarray:
     return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
 
-def _motions(grasps: RobotGraspSet, settings: MotionSettings) -> list[UseMotion | None]:
-    """Return the use motion that each grip must withstand; None for the lift only."""
-    if not settings.for_use or grasps.task is None:
-        return [None] * len(grasps)
-    known = load_use_motions().values()
-    return [motion_of(task, known) for task in grasps.task.tolist()]
-
-
 def squeeze_offsets(
     hand: Hand,
     grasps: RobotGraspSet,
@@ -282,24 +270,10 @@ def squeeze_offsets(
         stiffness = stiffness * belief.servo_stiffness[:, driven]
     mass = belief.object_mass
     up = rotate(quaternion_conjugate(belief.object_pose[:, 3:]), np.array([0.0, 0.0, 1.0]))
-    lifting = lift_loads(up, GRAVITY * mass, s.disturbance)
+    loads = lift_loads(up, GRAVITY * mass, s.disturbance)
     least = np.minimum(s.least_force + s.least_force_per_kg * mass, s.most_least_force)
-    motions = _motions(grasps, s)
-    torques = np.zeros_like(stiffness)
-    # Grasps with the same motion have the same number of loads.
-    for motion in dict.fromkeys(motions):
-        rows = np.array([i for i, other in enumerate(motions) if other is motion])
-        loads = lifting[rows]
-        if motion is not None:
-            of_use = [
-                use_loads(motion, hand, models[i], belief.object_pose[i], palm[i], joints[i], float(mass[i]))
-                for i in rows
-            ]
-            loads = np.concatenate([loads, np.array(of_use)], axis=1)
-        points = HandPoints(HandKinematics(hand, len(rows)))
-        grip = grip_of(points, around.rows(rows), [models[i] for i in rows], palm[rows], joints[rows])
-        # In use, all links in contact may carry load.
-        wanted = grasps.link_contacts[rows] | (motion is not None)
-        torques[rows] = squeeze_torques(grip, wanted, stiffness[rows], loads, least[rows])
-    torques = _setting(grasps, "force_scale", 1.0) * torques
+    points = HandPoints(HandKinematics(hand, len(grasps)))
+    grip = grip_of(points, around, models, palm, joints)
+    torques = squeeze_torques(grip, grasps.link_contacts, stiffness, loads, least)
+    torques *= _setting(grasps, "force_scale", 1.0)
     return np.clip(torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

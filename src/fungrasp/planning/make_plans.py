@@ -67,8 +67,7 @@ def plan(
     """
     robot, known, used, _ = as_robot_grasps(grasps, objects, hand, threads)
     selection = SelectionSettings.for_protocol(protocol, rollouts, for_use, other_places)
-    motions = MotionSettings(for_use=for_use)
-    planner = make_planner(policy, used, known, selection, threads=threads, motions=motions)
+    planner = make_planner(policy, used, known, selection, threads=threads)
     scene, parts = build_scene(used, known), []
     with shown_progress(progress, "planning", len(robot)) as show:
         for first in range(0, len(robot), BATCH):

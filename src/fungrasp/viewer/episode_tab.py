@@ -16,7 +16,7 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings, make_planner
+from fungrasp.planning import make_planner
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.policies import StudentPolicy, default_policy, make_policy
 from fungrasp.policies.registry import PLAN, REFERENCE
@@ -103,9 +103,7 @@ class LiveEpisode:
         say("planning")
         policy = make_policy(s.policy, self.hand, objects)
         selection = SelectionSettings.for_protocol("nominal", s.rollouts, False)
-        planner = make_planner(
-            s.policy, self.hand, objects, selection, threads=1, motions=MotionSettings(for_use=False)
-        )
+        planner = make_planner(s.policy, self.hand, objects, selection, threads=1)
         scene = build_scene(self.hand, objects)
         environment = LiftEnvironment(scene, 1, r, rng=np.random.default_rng(s.seed), threads=1)
         sample = draw_each(r, s.seed, np.array([0]), len(self.hand.joint_names))
