@@ -23,7 +23,7 @@ def human(tmp_path_factory):
 
 def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
     def few(protocol, rollouts=True, for_use=False, other_places=False):
-        small = SelectionSettings(candidates=2, confirmations=1, searches=0)
+        small = SelectionSettings(candidates=2, confirmations=1, searches=0, more_searches=0)
         return small if rollouts else replace(small, rollouts=None)
 
     monkeypatch.setattr(SelectionSettings, "for_protocol", few)

@@ -49,7 +49,12 @@ from fungrasp.training.train import POLICY
 UPDATES, ROUNDS = 42, 25
 DISTILL = DistillSettings(steps=2, teacher_rounds=1, updates=2, minibatch=16, kept_rounds=12)
 PLAN = SelectionSettings(
-    candidates=4, rollouts=RolloutSettings(hold_time=0.3), confirmations=1, searches=1, more=2
+    candidates=4,
+    rollouts=RolloutSettings(hold_time=0.3),
+    confirmations=1,
+    searches=1,
+    more_searches=0,
+    more=2,
 )
 OBJECTS = ("can", "tennis_ball", "mug", "banana")
 TOO_LONG = 900.0

@@ -36,7 +36,9 @@ def rows_of(names: list[str]) -> np.ndarray:
     return np.array([known.index(name) for name in names])
 
 
-@pytest.mark.parametrize("wrong", [{"candidates": 0}, {"confirmations": 0}, {"searches": -1}])
+@pytest.mark.parametrize(
+    "wrong", [{"candidates": 0}, {"confirmations": 0}, {"searches": -1}, {"more_searches": -1}]
+)
 def test_no_candidates_and_no_rollouts_are_refused(wrong):
     with pytest.raises(FungraspError, match="at least one plan"):
         SelectionSettings(**wrong)
@@ -46,7 +48,7 @@ def test_what_planning_costs_is_told_beforehand_and_afterwards():
     settings = SelectionSettings(3, replace(SHORT, randomization=NOMINAL), confirmations=2)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
     fewest, most = settings.rollouts_per_grasp
-    assert fewest == 2 and most == 3 + 4 + 3 * (24 + 4)
+    assert fewest == 2 and most == 3 + 4 + (3 + 9) * (24 + 4)
     assert p.rollouts is not None and (p.rollouts >= fewest).all() and (p.rollouts <= most).all()
     assert p.expected_success is not None and (p.expected_success > 0.5).all()
     assert SelectionSettings(rollouts=None).rollouts_per_grasp == (0, 0)
@@ -81,8 +83,16 @@ def test_a_grasp_is_searched_for_until_a_candidate_holds(made):
     assert p.object_name.tolist() == plan().object_name.tolist()
 
 
+def test_only_what_often_fails_is_searched_for_longer(made):
+    """No candidate is confirmed. The second grasp has one that holds, so it is done after the first search;
+    the first grasp has one in the second further search."""
+    settings = SelectionSettings(2, SHORT, confirmations=99, more=2, searches=0, more_searches=3)
+    planner(settings).plan(grasps_and_objects()[0], belief())
+    assert made == [(0, 2), (1, 1), (2, 1)]
+
+
 def test_where_nothing_holds_little_is_expected(made):
-    settings = SelectionSettings(2, SHORT, confirmations=2, more=2, searches=1)
+    settings = SelectionSettings(2, SHORT, confirmations=2, more=2, searches=1, more_searches=0)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
     assert p.expected_success is not None and p.expected_as_shown is not None
     assert p.expected_success[0] < 0.2 < 0.6 < p.expected_success[1]
@@ -171,7 +181,7 @@ def test_plans_are_made_on_a_table_at_zero_and_played_where_it_is(asked, known, 
 def test_plans_that_cannot_be_carried_out_are_not_tried() -> None:
     """Of the candidates only those that squeeze little are allowed: one of them is chosen; where none is
     allowed, one is given without any rollout."""
-    settings = SelectionSettings(8, SHORT, confirmations=1, searches=0, more=8)
+    settings = SelectionSettings(8, SHORT, confirmations=1, searches=0, more_searches=0, more=8)
     rows = rows_of(["can"])
     grasps, known = grasps_and_objects()[0].select(rows), belief().select(rows)
     allowed: list[float] = []

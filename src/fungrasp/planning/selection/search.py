@@ -149,15 +149,19 @@ class SearchPlanner:
         chosen: list[GraspPlan] = []
         order: list[np.ndarray] = []
         left = everyone
-        for search in range(s.searches + 1):
+        last = s.searches + s.more_searches
+        for search in range(last + 1):
             if search:
                 pool = self._varied_again(pool, left, beliefs, make, search, feasible)
             self._race(pool, left, roll, s.budget(search))
-            sure = self._sure(pool) if search < s.searches else np.ones(len(left), dtype=bool)
-            chosen.append(pool.of(np.flatnonzero(sure)).best(s.other_places))
-            order.append(left[sure])
-            pool, left = pool.of(np.flatnonzero(~sure)), left[~sure]
-            progress((len(everyone) - len(left) * (1 - (search + 1) / (s.searches + 1))) / len(everyone))
+            best = pool.best(s.other_places)
+            done = self._sure(pool) | (search == last)
+            if search >= s.searches:
+                done |= best.expected_as_shown >= PASSED
+            chosen.append(best.select(done))
+            order.append(left[done])
+            pool, left = pool.of(np.flatnonzero(~done)), left[~done]
+            progress((len(everyone) - len(left) * (1 - (search + 1) / (last + 1))) / len(everyone))
             if not len(left):
                 break
         return GraspPlan.join(chosen).select(np.argsort(np.concatenate(order)))

@@ -80,7 +80,8 @@ class SelectionSettings(CheckedRecord):
     """Settings of the search for a plan.
 
     The best-ranked candidate is tested until it holds the object as shown in ``confirmations`` rollouts in a
-    row. Failures lower its rank. If no candidate succeeds, the best are varied again, more widely.
+    row. Failures lower its rank. If no candidate succeeds, the best are varied again, more widely:
+    ``searches`` times, and up to ``more_searches`` times more while even the best one often fails.
     """
 
     candidates: int = 8
@@ -90,7 +91,10 @@ class SelectionSettings(CheckedRecord):
     confirmations: int = 3
     """Number of rollouts, all as shown, that confirm a candidate."""
     searches: int = 3
-    """Largest number of further searches."""
+    """Largest number of further searches while no candidate is confirmed."""
+    more_searches: int = 9
+    """Largest number of searches after these, while the best candidate is expected to hold the object as
+    shown in less than ``search.PASSED`` of the worlds."""
     more: int = 24
     """Candidates per further search."""
     parents: int = 3
@@ -112,7 +116,7 @@ class SelectionSettings(CheckedRecord):
         """
         super().__post_init__()
         numbers = self.candidates, self.confirmations, self.more, self.parents
-        if min(numbers) < 1 or self.searches < 0:
+        if min(numbers) < 1 or min(self.searches, self.more_searches) < 0:
             raise FungraspError(
                 f"there must be at least one plan to choose from, and one rollout, not {self}"
             )
@@ -136,15 +140,17 @@ class SelectionSettings(CheckedRecord):
         other = OTHER_PLACES if other_places else 0.0
         if not rollouts:
             return cls(rollouts=None, for_use=for_use, other_places=other)
-        rolled = RolloutSettings()
+        rolled, most = RolloutSettings(), cls.more_searches
         if protocol == "reality":
-            # Short rollouts are too optimistic: they find 56 % as shown, the test finds 43 %.
+            # Short rollouts are too optimistic: they find 56 % as shown, the test finds 43 %. Longer searches
+            # would keep a robot waiting for minutes.
+            most = 0
             rolled = RolloutSettings(REALITY_ROLLOUTS, rehearsal=1, rehearsed=REALITY_ROLLOUTS)
         if not for_use:
-            return cls(rollouts=rolled, other_places=other)
-        # The use motion prolongs the hold. One further search: if it fails, later ones rarely help.
+            return cls(rollouts=rolled, more_searches=most, other_places=other)
+        # The use motion prolongs the hold.
         use = replace(rolled, for_use=True, hold_time=0.8)
-        return cls(rollouts=use, searches=1, for_use=True, other_places=other)
+        return cls(rollouts=use, searches=1, more_searches=most, for_use=True, other_places=other)
 
     def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:
         """Return the settings for a device; a GPU runs the rollouts of many grasps together."""
@@ -159,7 +165,7 @@ class SelectionSettings(CheckedRecord):
         """Smallest and largest number of simulated episodes per grasp."""
         if self.rollouts is None:
             return 0, 0
-        return self.confirmations, self.budget(0) + self.searches * self.budget(1)
+        return self.confirmations, self.budget(0) + (self.searches + self.more_searches) * self.budget(1)
 
     def budget(self, search: int) -> int:
         """Return the largest number of rollouts of a grasp in the first search (0) or a further one: one per
