@@ -190,7 +190,7 @@ def holds_as_shown(
     """
     share = shown.sum(axis=1) / np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
     thumb = ~(wanted & is_thumb).any(axis=1) | (shown & is_thumb).any(axis=1)
-    return thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9), thumb, share
+    return thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9), np.asarray(thumb), share
 
 
 class ShownJudge:

@@ -156,7 +156,7 @@ class SearchPlanner:
             self._race(pool, left, roll, s.budget(search))
             best = pool.best(s.other_places)
             done = self._sure(pool) | (search == last)
-            if search >= s.searches:
+            if best.expected_as_shown is not None and search >= s.searches:
                 done |= best.expected_as_shown >= PASSED
             chosen.append(best.select(done))
             order.append(left[done])
