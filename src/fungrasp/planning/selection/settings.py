@@ -148,9 +148,9 @@ class SelectionSettings(CheckedRecord):
             rolled = RolloutSettings(REALITY_ROLLOUTS, rehearsal=1, rehearsed=REALITY_ROLLOUTS)
         if not for_use:
             return cls(rollouts=rolled, more_searches=most, other_places=other)
-        # The use motion prolongs the hold.
+        # The use motion prolongs the hold. One further search: if it fails, later ones rarely help.
         use = replace(rolled, for_use=True, hold_time=0.8)
-        return cls(rollouts=use, searches=1, more_searches=most, for_use=True, other_places=other)
+        return cls(rollouts=use, searches=1, more_searches=0, for_use=True, other_places=other)
 
     def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:
         """Return the settings for a device; a GPU runs the rollouts of many grasps together."""
